@@ -1,5 +1,6 @@
 """The command st evaluate on drives with known errors, and on invalid files."""
 
+import hashlib
 import json
 import re
 
@@ -161,14 +162,18 @@ def test_output_folder_is_not_overwritten(folder):
 def test_model_file_is_evaluated_as_the_augmented_model(folder, tmp_path):
     base, _ = folder
     model = tmp_path / "model.yaml"
+    digest = hashlib.sha256((base / "data" / "weave.csv").read_bytes()).hexdigest()
     model.write_text(
-        'base: kinematic\neffects:\n  steering_offset:\n    angle: {value: 0.02, unit: "rad", source: "x"}\n')
-    result = evaluate(base / "data" / "weave.csv", "--vehicle", base / "car.yaml", "--output", tmp_path / "o",
+        'base: kinematic\neffects:\n  steering_offset:\n    angle: {value: 0.02, unit: "rad", source: "x"}\n'
+        f'provenance:\n  data: {{"weave: weave.csv": "{digest}"}}\n')
+    result = evaluate(base / "data", "--vehicle", base / "car.yaml", "--output", tmp_path / "o",
                       "--model", "kinematic", "--model", model, "--figures", "")
-    assert result.exit_code == 0, result.output
-    models = json.loads((tmp_path / "o" / "evaluation.json").read_text())["runs"]["weave"]
+    content = json.loads((tmp_path / "o" / "evaluation.json").read_text())
+    models = content["runs"]["labelled"]
     assert list(models) == ["kinematic", "augmented"]
     assert abs(models["augmented"]["hindsight"]["lateral"]["mean"]) > 0.3
+    assert result.exit_code == 1  # due to the short drive
+    assert [run for run in content["runs"] if "fitted" in str(content["about"][run]["warnings"])] == ["labelled"]
 
 
 @pytest.mark.slow

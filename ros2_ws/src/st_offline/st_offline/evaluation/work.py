@@ -5,7 +5,7 @@ import re
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -28,6 +28,7 @@ from st_core.planned_inputs import SLIP_FREE_ANGLE, interpolate_plan, path_input
 from st_core.vehicle import VehicleParameters
 from st_recordings.runs import LoadedRun, ReadSettings, RunError, RunSource, read
 from st_recordings.runs.csv_table import read_header
+from st_recordings.runs.errors import log_warnings
 from st_recordings.runs.run_types import summarise_alignment
 
 from ..bands.bands_report import Scorer, collect_intervals, pool_sums, sum_contributions
@@ -98,6 +99,7 @@ def evaluate_run(source: RunSource, task: Task, progress: Progress | None = None
 def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunReport:
     times = [time.perf_counter()]
     run = read(source, task.vehicle, task.read_settings)
+    run = _warn_of_fitted_models(source, run, task)
     times.append(time.perf_counter())
     models, prediction = load_models(task), task.settings.prediction
     name = to_file_name(source.name)
@@ -134,6 +136,14 @@ def _evaluate(source: RunSource, task: Task, progress: Progress | None) -> RunRe
                      _collect_metadata(run, evaluation, list(future_inputs)), tables.summarise_by_model(evaluation),
                      tables.summarise_by_second(evaluation), tables.summarise_by_bin(evaluation),
                      tables.summarise_by_manoeuvre(evaluation, parts), figures, sums, findings, seconds)
+
+
+def _warn_of_fitted_models(source: RunSource, run: LoadedRun, task: Task) -> LoadedRun:
+    digests = set(run.provenance["files"].values())
+    fitted = [f"{source.path}: {Path(name).name} was fitted to this recording: its errors here are not held-out errors"
+              for name, file in task.models.items() if file and digests <= set(file.provenance.data.values())]
+    log_warnings(fitted)
+    return replace(run, warnings=(*run.warnings, *fitted))
 
 
 def _collect_metadata(run: LoadedRun, evaluation: LogEvaluation, inputs_ahead: list[Mode]) -> dict[str, Any]:
