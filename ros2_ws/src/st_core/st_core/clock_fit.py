@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
+from scipy.integrate import trapezoid
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d
 from scipy.signal import butter, sosfiltfilt, sosfreqz
@@ -85,7 +86,7 @@ def rate_noise(interval: float, cutoff: float) -> float:
     interval = max(interval, 1.0 / RATE)
     frequency, response = sosfreqz(butter(4, cutoff, fs=RATE, output="sos"), 4096, fs=RATE)
     gain = np.square(np.abs(response) * np.sinc(frequency * interval)) * np.sin(2.0 * np.pi * frequency / RATE) * RATE
-    return float(np.sqrt(2.0 * interval * np.trapezoid(gain**2, frequency)))
+    return float(np.sqrt(2.0 * interval * trapezoid(gain**2, frequency)))
 
 
 def masked_correlation(reference: Series, other: Series, minimum_overlap: float) -> tuple[np.ndarray, np.ndarray]:

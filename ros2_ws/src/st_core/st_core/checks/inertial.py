@@ -187,7 +187,7 @@ def _compute_residual_fractions(pair: Pair, offsets: Sequence[float], cutoff: fl
     candidates = [derived[np.isin(rows, common)] for rows, derived in series]
     best = max(candidates, key=lambda derived: abs(correlate(derived, values)))
     terms = np.stack([best, np.ones(len(best))], axis=1)
-    residual = values - terms @ np.linalg.lstsq(terms, values)[0]
+    residual = values - terms @ np.linalg.lstsq(terms, values, rcond=None)[0]
     rho = max(correlate(residual[delay:], residual[:-delay]), 0.0)
     r = [correlate(*(u[delay:] - rho * u[:-delay] for u in (derived, values))) for derived in candidates]
     return [max(1.0 - correlation**2, MIN_RESIDUAL_FRACTION) for correlation in r], len(common)

@@ -266,7 +266,9 @@ def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MI
     weights, distance_ratio = integrated_speed[moving], np.nan
     if len(weights) >= MIN_WINDOWS and weights.any():
         ratio = distance[moving] / np.maximum(weights, 1e-12)
-        distance_ratio = _reject_constant(float(np.quantile(ratio, 0.5, weights=weights, method="inverted_cdf")))
+        order = np.argsort(ratio)  # weighted median; np.quantile has no weights in numpy 1, which ROS 2 Jazzy contains
+        cumulative = np.cumsum(weights[order])
+        distance_ratio = _reject_constant(float(ratio[order][np.searchsorted(cumulative, 0.5 * cumulative[-1])]))
     yaw_rate_ratio = _fit_slope(windows.change(motion.yaw), windows.change(integrated_rate))
     if len(windows) < 2:
         return Ratios(distance_ratio, yaw_rate_ratio, np.nan, np.nan)
@@ -296,7 +298,7 @@ def _fit_slope(y: np.ndarray, x: np.ndarray) -> float:
     prior = (len(y) * MIN_TURN**2) / max(float(np.square(x).mean()), 1e-300)
     for _ in range(SLOPE_ITERATIONS):
         normal = np.array([[weights @ x**2, weights @ x], [weights @ x, weights.sum() + prior]])
-        slope, intercept = np.linalg.lstsq(normal, [weights @ (x * y), weights @ y])[0]
+        slope, intercept = np.linalg.lstsq(normal, [weights @ (x * y), weights @ y], rcond=None)[0]
         residual = np.abs(y - slope * x - intercept)
         weights = 1.0 / np.maximum(1.0, residual / (3.0 * max(float(np.median(residual)), 1e-12)))
     return _reject_constant(float(slope))

@@ -311,7 +311,7 @@ def _should_change(name: str, begin: float, end: float, motion: Motion, resoluti
     if name == "road_wheel_angle":  # while the wheel is held, as at its stop, curvature changes with speed only
         speed = motion.velocity_x[in_interval]
         curvature, terms = expected / speed, np.stack([np.ones_like(speed), speed**2], axis=1)
-        residual = curvature - terms @ np.linalg.lstsq(terms, curvature)[0]
+        residual = curvature - terms @ np.linalg.lstsq(terms, curvature, rcond=None)[0]
         return bool(change > min_change and np.ptp(np.percentile(residual, [5, 95]))
                     > min_curvature_change * np.median(np.abs(curvature)))
     return bool(change > max(min_change, ROUNDING_STEPS * resolution if name in CHANNELS_WITH_SAME_UNIT else 0.0))
