@@ -95,7 +95,7 @@ SETTINGS: Mapping[str, Setting] = MappingProxyType({row[0]: Setting(*row) for ro
 
 IDEAL: Settings = MappingProxyType({s.name: s.null for s in SETTINGS.values()})
 
-# With these values, the paper's three models have the same prediction errors as with the real car (test_pattern.py).
+# The models of the paper have errors like those with the real car in S3, S4 and S7 (test_pattern.py) with these values.
 # The front axle stiffness of the file includes compliance, roll steer and load transfer; tyres alone are stiffer.
 REALISTIC: Settings = MappingProxyType({
     **IDEAL, "steering_lag": 0.04, "steering_compliance": 1.5e-6, "roll_steer": -0.03, "ackermann": 0.6,

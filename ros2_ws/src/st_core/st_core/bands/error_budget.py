@@ -7,7 +7,7 @@ and the measured pose at t, with the white noise of this recording. The derivati
 predictions with steps of one standard deviation, along and across the predicted heading; the errors are along and
 across the measured heading, which is nearly the same. The residual contains errors of the model structure, parameters
 without an uncertainty, slow sensor errors, and noise of the inputs; it is negative if the uncertainties exceed the
-errors. Only hindsight is decomposed. Checked by: test_bands_error_budget.py.
+errors. Only the mode `hindsight` is decomposed. Checked by: test_bands_error_budget.py.
 """
 
 import contextlib

@@ -253,7 +253,7 @@ def is_near(value: float, target: float, factor: float = SAME_RATIO_FACTOR) -> b
 
 def compute_ratios(motion: Motion, length: float = 1.0, min_distance: float = MIN_DISTANCE) -> Ratios:
     """Ratios of channels in windows of `length` [s], halved while the median change of the course
-    between windows exceeds MAX_MEDIAN_TURN, as for a scale model. min_distance: least motion in a used window [m]."""
+    between windows exceeds MAX_MEDIAN_TURN, as for a 1:10 car. min_distance: least motion in a used window [m]."""
     windows = motion.make_windows(length, max(MAX_GAP, 0.5 * length))
     displacement = windows.change(motion.position)
     distance, integrated_speed = np.abs(displacement), windows.integral(motion.speed)

@@ -65,7 +65,7 @@ def correct_units(motion: Motion) -> tuple[Motion, list[Finding]]:
         motion, finding = step(motion)
         findings += [finding] if finding else []
     clockwise, offset = (find(findings, name) for name in ("yaw_convention", "yaw_offset"))
-    if clockwise and clockwise.advice and offset and offset.advice:  # merged for a clockwise yaw not from north
+    if clockwise and clockwise.advice and offset and offset.advice:  # a clockwise yaw with another zero than north
         correct = {channel: {**values} for channel, values in clockwise.advice.entry["correct"].items()}
         correct["yaw"]["add"] += offset.advice.entry["correct"]["yaw"]["add"]
         text = f"{clockwise.text.partition(':')[0]}, but yaw 0 is not north; expected: yaw from east, counter-clockwise"

@@ -148,7 +148,7 @@ class CandidateEffect:
     kind: str
     parameters: Mapping[str, float]
     gain: float  # relative reduction of the RMS error [1]
-    verdict: str  # the rule of `decision` that applied; "included" if the effect overlaps one of the model
+    verdict: str  # the rule of `decision` that applied; "included" if it overlaps an effect of the model
     reason: str  # of the verdict
 
 

@@ -136,7 +136,7 @@ class Effect:
     kind: ClassVar[str]  # one of EFFECT_KINDS
     slot: ClassVar[str]  # one of SLOTS, where it acts
     parameters: ClassVar[tuple[Parameter, ...]]
-    # Effects that are hard to separate from this one, according to the sensitivities of a single-track car on circle,
+    # Effects that are hard to separate from this one, according to the sensitivities of the model in circle,
     # step, sweep and ramp_to_limit. It is enough that one of the two names the other.
     confounded_with: ClassVar[tuple[str, ...]] = ()
     needs: ClassVar[tuple[str, ...]] = ()  # channels required to observe the effect and separate it from others
