@@ -14,15 +14,15 @@ from st_core.types import Number
 
 from .checks import CounterCheck, Mode
 from .extraction import raw_range, strip_padding
-from .ins_time import replace_gps_time, split_unix_time
+from .ins_time import split_unix_time
 from .plausibility import Plausibility
 from .signals import WRAPPED_SIGNALS, MessageSpec, SignalSpec, SignalTable, load_table
 
 
 @dataclass(frozen=True)
 class DecodedFrame:
-    """One decoded frame, received at time_ns [ns since 1970]. values: by canonical name, in SI units. valid: false if a
-    counter or checksum in mode `warn` was wrong."""
+    """One decoded frame, received at time_ns [ns since 1970]. values: by canonical name, in SI units; parts of
+    GPS time as in `ins_time.replace_gps_time`. valid: false if a counter or checksum in mode `warn` was wrong."""
 
     message: str
     time_ns: int
@@ -118,7 +118,7 @@ class Decoder:
         if not values:  # a multiplexed frame without any signal of the table
             return None
         statistics.last_seen_ns = time_ns
-        return DecodedFrame(spec.name, time_ns, replace_gps_time(values), reaction is Mode.OFF)
+        return DecodedFrame(spec.name, time_ns, values, reaction is Mode.OFF)
 
     def plausibility_faults(self) -> list[str]:
         """Faults of the signals with implausible values that currently cause messages to be withheld."""

@@ -5,6 +5,7 @@ import math
 import struct
 import time
 from collections import deque
+from collections.abc import Mapping
 from types import SimpleNamespace
 
 import can
@@ -21,6 +22,7 @@ from std_msgs.msg import Header
 
 from .decode import DecodedFrame, Decoder, SteeringCalibration
 from .health import Health
+from .ins_time import replace_gps_time
 from .receiver import BusState, Receiver
 from .signals import CANONICAL_SIGNALS
 from .transport import check_channel, make_id_filters, open_bus
@@ -127,9 +129,9 @@ class CanedgeBridge(Node):
             self._steering.publish(Steering(
                 header=_make_header(decoded.time_ns - self._latency_ns), valid=decoded.valid,
                 steering_wheel_angle=steering_wheel_angle, road_wheel_angle=road_wheel_angle))
-        if self._wheel_speeds.has_subscribers() and (fields := _select_fields(decoded, _WHEEL_SPEEDS)):
+        if self._wheel_speeds.has_subscribers() and (fields := _select_fields(decoded.values, _WHEEL_SPEEDS)):
             self._wheel_speeds.publish(WheelSpeeds(header=_make_header(decoded.time_ns), valid=decoded.valid, **fields))
-        if self._ins_on_can.has_subscribers() and (fields := _select_fields(decoded, _INS)):
+        if self._ins_on_can.has_subscribers() and (fields := _select_fields(replace_gps_time(decoded.values), _INS)):
             self._ins_on_can.publish(InsOnCan(header=_make_header(decoded.time_ns), **fields))
 
     def _publish_frames(self) -> None:
@@ -192,11 +194,11 @@ def _make_header(time_ns: int) -> Header:
     return Header(stamp=from_nanoseconds(time_ns))
 
 
-def _select_fields(decoded: DecodedFrame, names: dict[str, str]) -> dict[str, float]:
+def _select_fields(values: Mapping[str, float], names: dict[str, str]) -> dict[str, float]:
     """Value of each field in `names` (signal -> field): NaN if the frame lacks the signal; empty if it lacks all."""
-    if not any(name in decoded.values for name in names):
+    if not any(name in values for name in names):
         return {}
-    return {field: decoded.values.get(name, math.nan) for name, field in names.items()}
+    return {field: values.get(name, math.nan) for name, field in names.items()}
 
 
 def main() -> int:

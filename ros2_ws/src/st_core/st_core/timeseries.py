@@ -125,6 +125,9 @@ class TimeSeries:
 
     def row_at(self, time_ns: int) -> tuple[float, ...] | None:
         """The row at an instant, interpolated linearly; None where the signal is unknown."""
+        after = int(np.searchsorted(self.times, time_ns))
+        if after < len(self) and self.times[after] == time_ns:
+            return tuple(self.rows[after].tolist())
         row = self.sample(np.array([time_ns]))[0]
         return None if np.isnan(row[0]) else tuple(row.tolist())
 
