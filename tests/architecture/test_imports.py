@@ -4,11 +4,13 @@ import ast
 import importlib
 import inspect
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -279,3 +281,36 @@ def test_names_taken_from_the_packages_exist(folder: str) -> None:
                     if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name)
                     and node.value.id in modules and not hasattr(modules[node.value.id], node.attr)]
     assert missing == []
+
+
+BESIDE_ROS = """
+import importlib.abc, sys
+class Refuse(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in NAMES:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+NAMES = set(sys.argv.pop(1).split(","))
+sys.meta_path.insert(0, Refuse())
+from st_cli.__main__ import main
+main()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("arguments", "status", "text"), [
+    (["check", "examples/faulty", "--car", "hyundai_genesis", "--output", "report"], 0, "warning x_scale"),
+    (["evaluate", "examples/data", "--car", "hyundai_genesis", "--output", "report"], 0, "report.html"),
+    (["check", "log.parquet"], 2, "cannot be read without the Python package pandas; read it without a sourced"),
+])
+def test_commands_work_with_the_packages_beside_a_sourced_ros(arguments, status, text, tmp_path):
+    """A sourced ROS 2 has numpy 1.26; then ./st leaves out the section `offline` of requirements.txt."""
+    (_, *pins) = (ROOT / "requirements.txt").read_text().partition("# --- offline ---")[2].splitlines()
+    missing = {re.sub("[-_.]+", "-", pin.partition("==")[0]).lower() for pin in pins if "==" in pin}
+    modules = [module for module, names in metadata.packages_distributions().items()
+               if missing.issuperset(re.sub("[-_.]+", "-", name).lower() for name in names)]
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    (tmp_path / "log.parquet").write_bytes(b"PAR1")
+    run = subprocess.run([sys.executable, "-c", BESIDE_ROS, ",".join(modules), *arguments], cwd=tmp_path,
+                         capture_output=True, text=True, check=False,
+                         env=os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)})
+    assert run.returncode == status and text in " ".join((run.stdout + run.stderr).split()), run.stderr

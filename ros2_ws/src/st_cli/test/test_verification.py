@@ -12,6 +12,7 @@ from command_line import st
 from mcap.reader import make_reader
 from rich.console import Console
 from ros_messages import STORE, definition, header, odometry, serialise, stamp
+from scipy.integrate import trapezoid
 from st_core.evaluation import Evaluator
 from st_core.prediction import PredictionSettings, Predictor, Start, configuration_hash
 from st_core.types import InsSample
@@ -39,8 +40,8 @@ def path(time: float) -> tuple[float, float]:
     """x and y [m] after driving for `time` [s] at 8 + sin t and -0.1 cos t m/s, yaw 0.3 sin t."""
     t = np.linspace(0.0, time, 200)
     yaw, forward, left = 0.3 * np.sin(t), 8.0 + np.sin(t), -0.1 * np.cos(t)
-    return (float(np.trapezoid(forward * np.cos(yaw) - left * np.sin(yaw), t)),
-            float(np.trapezoid(forward * np.sin(yaw) + left * np.cos(yaw), t)))
+    return (float(trapezoid(forward * np.cos(yaw) - left * np.sin(yaw), t)),
+            float(trapezoid(forward * np.sin(yaw) + left * np.cos(yaw), t)))
 
 
 class LiveBag:

@@ -27,8 +27,6 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
                       files: Sequence[Path] = (), ins_topics: str | None = None) -> LoadedRun | None:
     """Reads the drive; None if no message contains a channel of a drive. Raises RunError. ins_topics: separated by
     commas; their channels are not read from other topics. Other arguments: see `read_bag`."""
-    import pandas as pd
-
     storage = open_bag(path, files)
     storage.use_definitions({topic.type_name for topic in storage.topics})
     parts = _read_topics(storage, ins_topics)
@@ -47,11 +45,9 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
                            "name the right one with --steering-topic")
     aligned, notes = storage.align_stamps([(name, stamps) for name, stamps, _ in parts])
     warnings = [f"{path}: {note}" for note in notes]
-    frames = [pd.DataFrame(part, index=times)[stamps != 0]
-              for times, (_, stamps, part) in zip(aligned, parts, strict=True)]
-    merged = pd.concat([frame[~frame.index.duplicated()] for frame in frames], axis=1, sort=True)
-    text = merged.set_axis(merged.index / 1e9).to_csv(header=False, lineterminator="\n")
-    table = parse_table(path, ["t [s]", *merged.columns], text, ",", Layout(), warnings)
+    merged = _merge_topics(aligned, parts)
+    lines = (",".join(map(repr, row)) for row in zip(*(values.tolist() for values in merged.values()), strict=True))
+    table = parse_table(path, [*merged], "\n".join(lines), ",", Layout(), warnings)
     velocity_column = table.sources["velocity_x"].name if "velocity_x" in table.sources else ""
     frame_id = next((_find_fields(storage, topic)[2] for topic in storage.topics
                      if velocity_column.startswith(f"{topic.name}/")), "")
@@ -65,6 +61,21 @@ def read_bag_as_table(path: Path, vehicle: VehicleParameters | None, steering: S
         if "may each" in problem:
             advice = "name the topics of the INS with --odometry-topic, separated by commas; or "
         raise RunError(path, problem, advice + EXPORT_ADVICE) from None
+
+
+def _merge_topics(times: Sequence[np.ndarray], parts: Sequence[tuple[str, np.ndarray, dict[str, np.ndarray]]]
+                  ) -> dict[str, np.ndarray]:
+    """Time [s] and the columns of all topics at all their times, NaN where a topic has no message. times: of each topic
+    [ns]. parts: (topic, stamps, columns); messages with stamp 0 are left out, of equal times all but the first."""
+    kept = [np.flatnonzero(stamps)[np.unique(topic_times[stamps != 0], return_index=True)[1]]
+            for topic_times, (_, stamps, _) in zip(times, parts, strict=True)]
+    all_times = np.unique(np.concatenate([topic_times[rows] for topic_times, rows in zip(times, kept, strict=True)]))
+    merged = {"t [s]": all_times / 1e9}
+    for topic_times, rows, (_, _, columns) in zip(times, kept, parts, strict=True):
+        for name, values in columns.items():
+            merged[name] = np.full(len(all_times), np.nan)
+            merged[name][np.searchsorted(all_times, topic_times[rows])] = values[rows]
+    return merged
 
 
 def _read_topics(storage: Storage, ins_topics: str | None) -> list[tuple[str, np.ndarray, dict[str, np.ndarray]]]:

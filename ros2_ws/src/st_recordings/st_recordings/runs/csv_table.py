@@ -396,7 +396,7 @@ def _read_cells(file: Path, lines: list[str], delimiter: str, names: list[str], 
     numbers = np.full((len(lines), len(names)), np.nan)
     with convert_errors(file, "a row cannot be read", "correct or remove that row", ValueError):
         numbers[:, list(channels)] = np.loadtxt(
-            lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', usecols=list(channels),
+            lines, delimiter=delimiter, ndmin=2, comments=None, quotechar='"', encoding=None, usecols=list(channels),
             converters={number: make_converter(units.get(channel, "")) for number, channel in channels.items()})
     if time is not None and np.isnan(numbers[0, time.column]) and (
             seconds := read_stamps(file, read_texts(time.column), warnings)) is not None:

@@ -56,8 +56,8 @@ def convert_errors(path: Path, fault: str, advice: str, *types: type[Exception])
     try:
         yield
     except ModuleNotFoundError as error:
-        raise RunError(path, f"cannot be read without the Python package {error.name}", f"install it, with pip install "
-                       f"{error.name}, or export the file as .csv") from None
+        advice = f"read it without a sourced ROS 2, install it by pip install {error.name}, or export the file as .csv"
+        raise RunError(path, f"cannot be read without the Python package {error.name}", advice) from None
     except types as error:
         raise error if isinstance(error, RunError) else RunError(path, f"{fault} ({shorten(error)})", advice) from None
 
