@@ -102,8 +102,8 @@ class Health:
         if source.is_done:
             return Check("stream", OK, "replay finished", values)
         if self.last_packet_at == _NEVER:
-            return Check("stream", ERROR, f"no NCOM packet yet ({source.name}: {source.datagrams} datagrams "
-                         "received); check the address and port to which the unit sends, and the cable", values)
+            return Check("stream", ERROR, f"no NCOM packet yet ({source.name}, datagrams: {source.datagrams}); check "
+                         "the address and port to which the unit sends, and the cable", values)
         if age > self._silence_after:
             advice = ": check the unit, the cable, and that no other program uses the port"
             return Check("stream", ERROR if self._is_live else WARN,

@@ -160,7 +160,7 @@ def test_each_valid_packet_is_published_once(rig, drive, packet):
 def test_missing_stream_is_reported_with_the_port_and_the_number_of_datagrams(rig):
     rig = rig()
     rig.send(b"no NCOM", b"no NCOM")
-    text = f"(udp 127.0.0.1:{rig.port}: 2 datagrams received); check the address and port to which the unit sends"
+    text = f"(udp 127.0.0.1:{rig.port}, datagrams: 2); check the address and port to which the unit sends"
     assert rig.spin(lambda: text in rig.check("stream")[1]), rig.check("stream")
 
 

@@ -124,7 +124,7 @@ class AxleRegression:
             verdict = f"{text[0].upper()}{text[1:]}."
         else:
             slip = np.rad2deg(np.quantile(np.abs(self.samples.slip[self.samples.used]), SLIP_QUANTILE))
-            model_error = (f"a model error of {100 * self.model_error / self.stiffness:.1f} % is included"
+            model_error = (f"a model error of {100 * self.model_error / self.stiffness:.2g} % is included"
                            if np.isfinite(self.model_error) else "its dependence on the slip range is unknown")
             verdict = (f"{self.stiffness:.0f} N/rad, standard uncertainty "
                        f"{100 * self.uncertainty / self.stiffness:.1f} %, from {self.basis}. Mean slope over slip "

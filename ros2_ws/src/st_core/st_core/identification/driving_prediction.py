@@ -93,7 +93,7 @@ def fit_stiffness(logs: Sequence[DriveLog], vehicle: VehicleParameters, base: st
     estimates = []
     for estimate, slip in zip(result.estimates, find_largest_slip(logs, vehicle, settings), strict=False):
         relative_error = slip_range_uncertainty.get(estimate.parameter, 0.0) / max(abs(estimate.value), 1e-300)
-        model_error = (f"a model error of {100.0 * relative_error:.1f} % from its change with the slip range is "
+        model_error = (f"a model error of {100.0 * relative_error:.2g} % from its change with the slip range is "
                        "included" if slip_range_uncertainty else
                        "its change with the slip range is unknown: drive at small and large lateral accelerations")
         verdict = f"{estimate.verdict} {definition} from slip angles up to {np.rad2deg(slip):.1f} deg; {model_error}."

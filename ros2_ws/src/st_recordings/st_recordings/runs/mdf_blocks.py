@@ -13,7 +13,7 @@ Buffer = bytes | mmap.mmap
 _HEAD_LENGTH = 24  # bytes of a block before its links: name, reserved, length, number of links
 _UNFINISHED_MAGIC = b"UnFinMF "
 _COUNTERS_UNFINISHED, _LENGTH_UNFINISHED, _LIST_UNFINISHED = 1, 4, 16  # flags of an unfinalised file
-_MAX_INFLATION = 1032  # largest ratio of unpacked to packed bytes with deflate
+_MAX_INFLATION = (1032, 32768, 255)  # largest ratio of unpacked to packed bytes with deflate, zstd, LZ4
 _MAX_COMPRESSION_METHOD = 5  # methods with odd numbers transpose the records first
 _MAX_RECORD_SIZE = 65536  # bytes; a CAN FD frame has about 90
 _VARIABLE_LENGTH_GROUP, _BUS_EVENT, _REMOTE_MASTER = 1, 2, 8  # flags of a channel group
@@ -224,7 +224,8 @@ class _BlockChecker:
                     "<2sBxIQQ", self._data, block.content)
                 if content != name or method > _MAX_COMPRESSION_METHOD or (method % 2 and not columns):
                     raise DamageError(f"the block at byte {offset} has invalid compression parameters")
-                if block.content + 24 + packed_size > block.end or unpacked_size > _MAX_INFLATION * packed_size:
+                largest_size = _MAX_INFLATION[method // 2] * packed_size
+                if block.content + 24 + packed_size > block.end or unpacked_size > largest_size:
                     raise DamageError(f"the block at byte {offset} is too short to unpack to {unpacked_size} bytes")
                 size += unpacked_size
             elif block.name == b"##DL":
