@@ -10,8 +10,8 @@ class SteeringRatio(Effect):
     kind, slot = "vehicle parameters", "steering"
     confounded_with = ("front_stiffness", "roll_steer", "yaw_rate_scale", "speed_scale", "steering_map")
     combinations = ("steady-state yaw gain at 20 m/s",)
-    imitated_by = (f"a wrong wheelbase in the vehicle file, {REAR_STEERING}, a speed-dependent steering ratio or a "
-                   "locking differential")
+    imitated_by = (f"a wrong wheelbase in the vehicle file, {REAR_STEERING}, a speed-dependent steering ratio, a "
+                   "steering linkage without Ackermann geometry or a locking differential")
     applies_to = ANY
     order = 40
     parameter = Parameter("factor", "1", null=1.0, initial=1.05, bounds=(0.5, 2.0),
