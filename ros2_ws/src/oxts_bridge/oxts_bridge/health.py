@@ -63,7 +63,6 @@ class Health:
             values = {"datagrams": source.datagrams, **({"sender": source.sender} if source.sender else {}),
                       **{f"ignored from {address}": count for address, count in source.ignored_datagrams.items()}}
         if self.failures:
-            values["failed packets"] = self.failures
             return Check("source", ERROR, f"{self.failures} packets could not be published, see the log", values)
         if source.problem:
             return Check("source", ERROR, source.problem, values)
@@ -73,13 +72,16 @@ class Health:
         self._previous_ignored = source.competing_datagrams
         if ignored > 0:
             others = [name for name in source.ignored_datagrams if name != source.sender]
-            text = (f"{ignored} datagrams ignored since the last report; senders ignored so far: {', '.join(others)}; "
+            text = (f"datagrams ignored since the last report: {ignored}; senders ignored so far: {', '.join(others)}; "
                     "let only one program send from the address of the unit, and set sender_filter to it")
             return Check("source", WARN, f"{source.name} from {source.sender}: {text}", values)
         if source.ignored_datagrams and not source.sender:
             return Check("source", WARN, f"{source.name}: receives only from ignored senders "
                          f"({', '.join(source.ignored_datagrams)}); check sender_filter", values)
-        return Check("source", OK, source.name + (f" from {source.sender}" if source.sender else ""), values)
+        level, text = (WARN, ": another program has this port open; broadcasts reach both, datagrams to this computer "
+                             "only one: give each its own port") if source.is_shared else (OK, "")
+        name = source.name + (f" from {source.sender}" if source.sender else "")
+        return Check("source", level, name + text, values)
 
     def _check_stream(self, source: SourceStatus) -> Check:
         (rate, longest), counters = self._statistics.summarise_steps(), self._parser.counters

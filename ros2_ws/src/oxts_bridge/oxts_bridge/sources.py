@@ -65,6 +65,7 @@ class SourceStatus:
     problem: str = ""  # reason why no data can arrive, or empty
     is_done: bool = False  # a replay has reached its end
     sender: str = ""  # address in use
+    is_shared: bool = False  # another program had the UDP port open before
     datagrams: int = 0  # received datagrams, or packets of a replay
     # Number from each of the first 16 ignored senders, by address, or by address and port for the address in use.
     ignored_datagrams: dict[str, int] = field(default_factory=dict)
@@ -119,9 +120,11 @@ class UdpSource(Source):
         self._open_attempted.wait()
 
     def _run(self) -> None:
+        family = socket.AF_INET6 if ":" in self._address else socket.AF_INET
         while not self._stop.is_set():
             try:
-                with self._open() as sock:
+                with socket.socket(family, socket.SOCK_DGRAM) as sock:
+                    self._open(sock)
                     self._set_problem("")
                     self._receive(sock)
             except OSError as error:
@@ -129,18 +132,18 @@ class UdpSource(Source):
                                   "retrying every second")
                 self._stop.wait(RETRY_PERIOD)
 
-    def _open(self) -> socket.socket:
-        sock = socket.socket(socket.AF_INET6 if ":" in self._address else socket.AF_INET, socket.SOCK_DGRAM)
+    def _open(self, sock: socket.socket) -> None:
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+        sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        sock.settimeout(_WAKE_PERIOD)
         try:
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
-            sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
-            sock.settimeout(_WAKE_PERIOD)
             sock.bind((self._address, self._port))
-        except OSError:
-            sock.close()
-            raise
-        return sock
+            self.status.is_shared = False
+        except OSError:  # in use: opened too if the other program permits it
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            sock.bind((self._address, self._port))
+            self.status.is_shared = True
+        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # permit others, which receive broadcasts too
 
     def _receive(self, sock: socket.socket) -> None:
         ancillary = socket.CMSG_SPACE(_TIMESPEC.size)
@@ -166,11 +169,9 @@ class UdpSource(Source):
 
     def _accepts(self, address: str, data: bytes) -> bool:
         """Whether to use the datagram of a sender other than the one in use."""
-        if self._filter and address != self._filter:
-            return False
-        if time.monotonic() - self._last_packet_at > SENDER_TIMEOUT:
-            return True
-        return address == self.status.sender and self._continues(data)
+        is_silent = time.monotonic() - self._last_packet_at > SENDER_TIMEOUT
+        is_permitted = self._filter in ("", address)
+        return is_permitted and (is_silent or (address == self.status.sender and self._continues(data)))
 
     def _set_problem(self, problem: str) -> None:
         changed, self.status.problem = problem != self.status.problem, problem
@@ -206,12 +207,11 @@ class ReplaySource(Source):
         self._speed, self._loop = speed_factor, loop
 
     def _run(self) -> None:
-        while not self._stop.is_set():
-            self._play()
-            if not self._loop or self._stop.is_set():
-                break
+        self._play()
+        while self._loop and not self._stop.is_set():
             self.status.loops += 1
             self._on_restart()
+            self._play()
         self.status.is_done = not self._stop.is_set()
 
     def _play(self) -> None:

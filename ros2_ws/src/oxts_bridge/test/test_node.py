@@ -220,7 +220,8 @@ def test_second_unit_at_another_address_is_reported(rig, drive):
         rig.send(*drive(10))
         rig.messages("ins/odometry", 10)
         other.sendto(drive(1)[0], ("127.0.0.1", rig.port))
-        text = "1 datagrams ignored since the last report; senders ignored so far: 127.0.0.2; let only one program send"
+        text = ("datagrams ignored since the last report: 1; senders ignored so far: 127.0.0.2; let only one program "
+                "send")
         assert rig.spin(lambda: any(text in status.message and status.level == bytes([WARN])
                                     for array in rig.received["/diagnostics"] for status in array.status))
 
@@ -234,6 +235,15 @@ def test_busy_port_is_reported_and_opened_when_it_is_free(rig, drive):
     assert rig.spin(lambda: rig.check("source")[0] == OK)
     rig.send(*drive(5))
     assert rig.messages("ins/odometry", 5)
+
+
+def test_port_shared_with_another_program_is_reported(rig):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        other.bind(("127.0.0.1", 0))
+        rig = rig(udp_port=other.getsockname()[1])
+        assert rig.spin(lambda: rig.check("source")[0] == WARN)
+        assert "another program has this port open" in rig.check("source")[1]
 
 
 def test_trigger_event_is_published_once_with_its_own_time(rig, packet):

@@ -198,6 +198,7 @@ def test_two_programs_can_receive_on_one_port(udp, sink, port):
     first, second = udp(), udp()
     time.sleep(0.3)
     assert (first.status.problem, second.status.problem) == ("", "")
+    assert (first.status.is_shared, second.status.is_shared) == (False, True)
 
 
 def replay(path, sink, **options):

@@ -75,12 +75,13 @@ class PlannedInputs:
                        slip_free_angle=path.signals[SLIP_FREE_ANGLE])
 
     def sequence(self, start_ns: int, steps: int, step: float) -> InputSequence:
-        """Inputs on the half-step grid from a start [ns]; NaN outside the plan."""
+        """Inputs on the half-step grid from a start [ns]; NaN outside the plan. Raises StCoreError for steps < 0."""
+        if steps < 0:
+            raise StCoreError(f"plan: {steps} steps; at least 0 are needed")
         grid = half_step_grid(start_ns, steps, step)
-        slip_free = self.slip_free_angle
-        signals = {} if slip_free is None else {SLIP_FREE_ANGLE: self._interpolate(slip_free, grid)}
+        extra = {} if self.slip_free_angle is None else {SLIP_FREE_ANGLE: self._interpolate(self.slip_free_angle, grid)}
         return InputSequence(self._interpolate(self.road_wheel_angle, grid),
-                             self._interpolate(self.velocity_x_dot, grid), signals)
+                             self._interpolate(self.velocity_x_dot, grid), extra)
 
     def _interpolate(self, values: np.ndarray, grid_ns: np.ndarray) -> np.ndarray:
         return np.interp(grid_ns - grid_ns[0], self.time_ns - grid_ns[0], values, left=np.nan, right=np.nan)

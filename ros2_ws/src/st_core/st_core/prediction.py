@@ -74,13 +74,13 @@ def predict(model: str | Model, vehicle: VehicleParameters, state: VehicleState,
     inputs of the wrong length, a missing signal, an unknown model, substeps below 1, and a horizon that is not a whole
     number of steps.
 
-    Integration steps above 0.05 s are checked for stability at the initial speed (StepTooLongWarning, once); for the
-    limit see `integrate.lowest_stable_speed`.
+    Integration steps above the default step are checked for stability at the initial speed (StepTooLongWarning, once);
+    for the limit see `integrate.lowest_stable_speed`.
     """
     if substeps < 1:
         raise ConfigurationError(f"substeps: {substeps} is below 1")
     model = get_model(model)
-    if step > 0.05 * substeps and math.isfinite(state.velocity_x):
+    if step > PredictionSettings.step * substeps and math.isfinite(state.velocity_x):
         warn_if_step_too_long(model, vehicle, [abs(state.velocity_x)], step / substeps)
     p, steps = model.parameters(vehicle), step_count(horizon, step)
     signals = {} if isinstance(inputs, ControlInput) else inputs.signals

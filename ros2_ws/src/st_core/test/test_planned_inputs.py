@@ -32,6 +32,12 @@ def plan(seconds=6.0, points=61, **changes) -> PlannedInputs:
     return replace(PlannedInputs(START, time, np.full(points, 0.02), np.full(points, 0.5)), **changes)
 
 
+def test_negative_number_of_steps_is_rejected():
+    assert len(plan().sequence(START, 0, 0.05).road_wheel_angle) == 1
+    with pytest.raises(StCoreError, match="-1 steps"):
+        plan().sequence(START, -1, 0.05)
+
+
 def test_plan_of_the_true_inputs_equals_hindsight(leaf):
     settings = EvaluationSettings(SHORT)
     signals = settings.signals(wavy_drive())
