@@ -55,9 +55,6 @@ class Entry:
             raise self.error(key, "missing")
         return self._value[key]
 
-    def __contains__(self, key: str) -> bool:
-        return key in self._value
-
     def __iter__(self) -> Iterator[str]:
         return iter(self._value)
 

@@ -228,6 +228,30 @@ def save_json_groups(file: Path, columns: Columns) -> None:
     file.write_text(json.dumps({"car": "Leaf", "ins": ins, "can": can}))
 
 
+def save_packed_datasets(file: Path, columns: Columns) -> None:
+    """Integers with the factors and offsets of netCDF."""
+    with h5py.File(file, "w") as root:
+        for name, array in columns.items():
+            packed = root.create_dataset(name, data=np.round((array - array[0]) * 1e12).astype(np.int64))
+            packed.attrs.update(scale_factor=1e-12, add_offset=[array[0]])
+
+
+def save_json_series(file: Path, columns: Columns) -> None:
+    file.write_text(json.dumps({"series": [{"name": f"{name} [deg/s]" if name == "yaw_rate" else name, "data": (
+        np.degrees(array) if name == "yaw_rate" else array).tolist()} for name, array in columns.items()]}))
+
+
+def save_json_lines_with_name_and_data(file: Path, columns: Columns) -> None:
+    """Records of one instant each, which are no series."""
+    file.write_text("\n".join(json.dumps({"name": "car", "data": [1, 2], **record}) for record in nest(columns)))
+
+
+def save_parquet_with_long_cells(file: Path, columns: Columns) -> None:
+    """Texts of two lines, and lists that numpy prints in several lines."""
+    n = len(columns["t"])
+    pd.DataFrame({"note": ['a\n"b", c'] * n, "scan": [np.arange(90) / 7] * n, **columns}).to_parquet(file)
+
+
 def save_parquet_with_structs(file: Path, columns: Columns) -> None:
     pd.DataFrame(nest(columns)).to_parquet(file)
 
@@ -336,6 +360,8 @@ def test_drive_of_matlab_7_3_equals_the_one_of_the_csv_file(
     (save_parquet_with_date_index, ".parquet"), (save_parquet_with_structs, ".parquet"),
     (save_json_lines, ".jsonl"), (save_json_records, ".json"), (save_json_columns, ".json"),
     (save_json_split, ".json"), (save_json_index, ".json"), (save_json_rows, ".json"), (save_json_groups, ".json"),
+    (save_json_series, ".json"), (save_json_lines_with_name_and_data, ".jsonl"),
+    (save_parquet_with_long_cells, ".parquet"), (save_packed_datasets, ".h5"),
     (lambda file, columns: pd.DataFrame(columns).to_json(file, double_precision=12), ".json"),
     (lambda file, columns: pd.DataFrame(columns).to_parquet(file), ".parquet"), (save_parquet_with_index, ".parquet"),
     (lambda file, columns: pd.DataFrame(columns).to_feather(file), ".feather"), (save_arrow_stream, ".arrow")])

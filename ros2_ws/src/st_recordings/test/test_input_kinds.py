@@ -303,6 +303,10 @@ TABLES = [
     Table("units_after_commas.txt", lambda log: csv(rows(log), "\t".join(
         f"{name}, {unit}" for name, unit in zip(NAMES, ("s", "m", "m", "rad", "m/s", "m/s", "rad/s", "rad"),
                                                 strict=True)), "\t")),
+    *(Table(f"units_in_bars_{k}.csv", lambda log, mark=mark, form=form: csv(rows(log), mark.join(
+        form.format(name, unit) for name, unit in zip(NAMES, ("s", "m", "m", "rad", "m/s", "m/s", "rad/s", "rad"),
+                                                      strict=True)), mark)) for k, (mark, form) in enumerate(
+        ((";", "{} |{}|"), (";", "{}|{}"), ("\t", "{} |{}|"), (",", "{} |{}|")))),
     Table("magnitudes.csv", lambda log: csv([[*row, "0", "0", "0"] for row in rows(log)], ", ".join(
         [*NAMES, "|slip|", "|a|", "|b|"]))),
     Table("iso_signals.csv", lambda log: csv(rows(log), "t,x,y,IsoYawAngle,IsoVsLongitudinalVelocity,"

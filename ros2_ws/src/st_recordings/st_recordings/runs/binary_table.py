@@ -54,7 +54,8 @@ class _Vector(NamedTuple):
 def read_binary_table(file: Path) -> tuple[list[str], str, list[str]]:
     """(header, comma-separated rows, warnings) of a file. Raises RunError if it cannot be read or has no vectors."""
     warnings: list[str] = []
-    frame = _load_frame(file, -1, warnings)
+    frame = _load_frame(file, -1, warnings).apply(lambda column: column if column.dtype.kind in "biufmM" else
+                                                  column.map(lambda cell: " ".join(str(cell).split()), "ignore"))
     return [*map(str, frame.columns)], frame.to_csv(index=False, header=False, lineterminator="\n"), warnings
 
 
@@ -124,6 +125,8 @@ def _load_json(file: Path, size: int, warnings: list[str]) -> Any:
             stream.seek(0)
             content = _parse_json(file, stream.read(), warnings)
             records = _find_records(content)
+    if any(map(_are_series, records.values())):
+        return _join_signals(file, list(_find_signals(_make_vectors(content))))
     if records or not content or not isinstance(content, dict | list):
         return pd.json_normalize(_select_records(file, records, warnings))
     if isinstance(content, list):  # the names of the columns, then rows
@@ -141,11 +144,19 @@ def _load_json(file: Path, size: int, warnings: list[str]) -> Any:
 
 
 def _make_vectors(value: Any) -> Any:
-    """JSON content with lists of numbers as arrays."""
+    """JSON content with lists of numbers as arrays; null is NaN."""
     if isinstance(value, dict):
         return {name: _make_vectors(entry) for name, entry in value.items()}
-    is_vector = isinstance(value, list) and value and all(isinstance(number, float | int) for number in value)
-    return np.array(value, float) if is_vector else value
+    if isinstance(value, list) and value and all(isinstance(number, float | int | None) for number in value):
+        return np.array(value, float)
+    return [*map(_make_vectors, value)] if isinstance(value, list) else value
+
+
+def _are_series(rows: list[dict[str, Any]]) -> bool:
+    """Whether each record has a name of its own and all samples of a signal, as {"name": "vx", "data": [...]}."""
+    labels = {row[name] for row in rows for name in NAME_FIELDS if isinstance(row.get(name), str) and any(
+        isinstance(row.get(field), list) for field in hdf5.SAMPLE_FIELDS)}
+    return len(labels) >= len(rows) > 1
 
 
 def _parse_json(file: Path, text: str, warnings: list[str]) -> Any:
@@ -178,19 +189,14 @@ def _parse_json(file: Path, text: str, warnings: list[str]) -> Any:
     return records
 
 
-def _find_arrays(name: str, value: Any) -> Iterator[tuple[str, list[Any]]]:
-    if isinstance(value, list):
-        yield name, value
-    for key, entry in value.items() if isinstance(value, dict) else ():
-        yield from _find_arrays(key, entry)
-
-
 def _find_records(content: Any) -> dict[str, list[dict[str, Any]]]:
     """Kind -> its records, from arrays of objects: by the name of the array, by topic or sensor, and by the keys if no
     record has those of all others."""
     kinds: dict[str, list[dict[str, Any]]] = {}
-    for name, rows in _find_arrays("", content):
-        for row in rows:
+    entries: list[tuple[str, Any]] = [("", content)]
+    for name, value in entries:
+        entries += value.items() if isinstance(value, dict) else ()
+        for row in value if isinstance(value, list) else ():
             if isinstance(row, dict):
                 kinds.setdefault(str(row.get("topic", row.get("sensor", name or "(no topic)"))), []).append(row)
     for kind, rows in list(kinds.items()):

@@ -339,12 +339,12 @@ def describe_unknown_units(names: Sequence[str], sources: Mapping[str, ColumnSou
 
 def _split_name_and_unit(name: str) -> list[tuple[str, str]]:
     """Possible splits of a column name into (name, unit); if no unit is in brackets, the first is (whole name, "")."""
-    match = re.fullmatch(r"(.*?)[\s_]*[\[({]([^\])}]*)[\])}]\s*", name)
+    match = re.fullmatch(r"(.*?)[\s_]*[\[({]([^\])}]*)[\])}]\s*", re.sub(r"(?<=.)\|(.+)\|\s*$", r"[\1]", name))
     if match:
         base, unit = match.groups()
         return [(base, "" if unit.strip() in ("", "-") else unit)]
     words = _CAMEL_CASE.sub("_", name)
-    marks = [m.start() for m in re.finditer(r"[\s_,/.:-]+", words)]
+    marks = [m.start() for m in re.finditer(r"[\s_,/.:|-]+", words)]
     return [(name, ""), *((words[:at], words[at:]) for at in marks if at)]
 
 

@@ -285,15 +285,12 @@ def _split_header(header: str) -> tuple[list[str], str]:
     """(names of the columns, delimiter)."""
     # Names with units, as in "speed, m/s;yaw, deg", have one comma more than delimiters. At a tie, the first mark wins.
     text = re.sub('"[^"]*"', "", header)
-    delimiter = max(";\t|,", key=lambda mark: text.count(mark) - (mark == "," and ", " in text))
+    marks = ";\t," if set(text) & {";", "\t"} or re.search(r"\|[^|,]+\|\s*,", text) else "|,"  # "yaw |deg|;vx |m/s|"
+    delimiter = max(marks, key=lambda mark: text.count(mark) - (mark == "," and ", " in text))
     if delimiter not in header and len(header.split()) > 2:
         names = split_words(header)
         return names[names[0] in ("#", "%", "//"):], " "  # "# t x y" of numpy.savetxt
-    try:
-        names = next(csv.reader([header.strip("\r\n")], delimiter=delimiter, skipinitialspace=True), [])
-    except csv.Error:
-        names = header.split(delimiter)
-    return [name.strip(" '") for name in names], delimiter
+    return split_row(header, delimiter), delimiter
 
 
 def split_words(text: str) -> list[str]:

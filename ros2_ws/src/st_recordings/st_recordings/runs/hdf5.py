@@ -122,7 +122,8 @@ def _read_node(node: Any, path: str, objects: dict[str, str], parents: tuple[Any
     if node.dtype.kind not in "biuf" or not sizes or is_image:
         return None
     _check_samples(node)
-    array = np.squeeze(_to_native(node[()]))
+    factor, offset = (np.ravel(node.attrs.get(*packing))[0] for packing in (("scale_factor", 1), ("add_offset", 0)))
+    array = factor * np.squeeze(_to_native(node[()])) + offset  # packed, as netCDF defines it
     return array.T if matlab_class else array  # MATLAB stores transposed arrays
 
 
