@@ -193,8 +193,7 @@ def _find_records(content: Any) -> dict[str, list[dict[str, Any]]]:
     """Kind -> its records, from arrays of objects: by the name of the array, by topic or sensor, and by the keys if no
     record has those of all others."""
     kinds: dict[str, list[dict[str, Any]]] = {}
-    entries: list[tuple[str, Any]] = [("", content)]
-    for name, value in entries:
+    for name, value in (entries := [("", content)]):
         entries += value.items() if isinstance(value, dict) else ()
         for row in value if isinstance(value, list) else ():
             if isinstance(row, dict):
