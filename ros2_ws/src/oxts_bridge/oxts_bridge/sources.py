@@ -169,9 +169,8 @@ class UdpSource(Source):
 
     def _accepts(self, address: str, data: bytes) -> bool:
         """Whether to use the datagram of a sender other than the one in use."""
-        is_silent = time.monotonic() - self._last_packet_at > SENDER_TIMEOUT
-        is_permitted = self._filter in ("", address)
-        return is_permitted and (is_silent or (address == self.status.sender and self._continues(data)))
+        silent = time.monotonic() - self._last_packet_at > SENDER_TIMEOUT
+        return self._filter in ("", address) and (silent or (address == self.status.sender and self._continues(data)))
 
     def _set_problem(self, problem: str) -> None:
         changed, self.status.problem = problem != self.status.problem, problem

@@ -105,7 +105,7 @@ class _Input:
         self.signal, self._on_change = signal, on_change
         self.subscription = PolledSubscription(node, message_type, topic, QoSProfile(depth=QUEUE_DEPTH))
         self.lock = PublisherLock()
-        self.accepted_count = self.unusable_count = self.arrival_ns = 0
+        self.accepted_count = self.unusable_count = self.lost_count = self.arrival_ns = self._number = 0
         self.problem = ""
 
     def take_accepted(self) -> Iterator[Any]:
@@ -116,7 +116,8 @@ class _Input:
             self.lock.update(self.subscription.find_publisher_names())
         for message, arrival_ns, number in self.subscription.take(QUEUE_DEPTH, "publication_sequence_number"):
             if self.lock.accept(number, arrival_ns * NANOSECOND):
-                self.arrival_ns = arrival_ns
+                self.lost_count += max((number or 0) - self._number - 1, 0) if self._number else 0
+                self.arrival_ns, self._number = arrival_ns, number or 0
                 yield message
         if count > 1 or count < len(self.lock.names):
             self.lock.update(self.subscription.find_publisher_names())
@@ -130,7 +131,8 @@ class _Input:
         self.problem = problem
 
     def make_check(self) -> Check:
-        name, values = f"input {self.signal}", {"received": self.accepted_count, "unusable": self.unusable_count}
+        name, values = f"input {self.signal}", {"received": self.accepted_count, "unusable": self.unusable_count,
+                                                 "lost": self.lost_count}
         if self.problem:
             return Check(name, diagnostics.WARN, f"unusable: {self.problem}", values)
         if not self.accepted_count:
