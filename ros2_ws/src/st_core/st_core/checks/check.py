@@ -26,7 +26,7 @@ MAX_REAR_COMPLIANCE = 0.01  # rad s^2/m; rear cornering compliance (slip angle p
 MIN_PART_DURATION = 40.0  # s; shortest first and last part of a drive that are compared: 8 blocks of the bootstrap
 MAX_PART_DURATION = 300.0  # s; longest such part; it limits the computing time
 MIN_CHANGE = 0.5  # of `Finding.deviation`; if the parts differ by less, one correction removes at least half of it
-NOT_COMPARED = (  # between parts of a drive: the first three are constant, the other estimates depend on the driving
+NOT_COMPARED = (  # between parts of a drive: points on the car do not move, the last two depend on the driving
     "measuring_point", "position_reference", "position_side", "heading_misaligned", "steering_unrelated")
 LEVEL_SCALES = "velocity_scale", "position_scale", "yaw_rate_scale"  # findings that a slope or bank may cause
 VELOCITY_CLOCK_LAGS = "yaw_rate_lag", "acceleration_x_lag", "acceleration_y_lag", "steering_lag"

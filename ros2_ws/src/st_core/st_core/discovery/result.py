@@ -182,7 +182,7 @@ class Power:
 class PowerAnalysis:
     """Power of the tests on these drives."""
 
-    powers: tuple[Power, ...]  # for three sizes of each effect; if undetectable and predicted, also a detectable one
+    powers: tuple[Power, ...]  # for three sizes of each effect; predicted power: also for a detectable size
     alarms: int  # number of drives, simulated without an effect, in which an effect was reported
     simulated_drives: int  # number of drives simulated without an effect; 0 if not measured
     measured: bool  # on simulated drives (--simulate-power); False: predicted from the curvature of the loss

@@ -14,7 +14,7 @@ class Limits:
     """Thresholds of the decisions of a discovery, all above 0. Raises ConfigurationError naming one that is not."""
 
     # Significance level of an effect (corrected for the whole library), of its variation between subsets of the data,
-    # of the rejection of the null by redundant sensors, and of the path improvement by a relation; differences of
+    # of the rejection of the null by redundant sensors, and of the lower position error with a relation; differences of
     # combinations from the vehicle file (`unseparated_combinations`) are always tested at the default [1].
     false_alarm: float = 0.01
     # p-value above which a difference is undecided (between two effects, from the null, or from redundant sensors), and

@@ -50,7 +50,7 @@ class Parameter:
     identity: str = ""  # name of the estimate of the same quantity in `st_core.checks.check`, with equal unit and sign
     theory: float | None = None  # physical value, if it is the same for every car
     quantity: str = ""  # key of the vehicle file to which the value is added, if no hook `vehicle` or `fold` does so
-    family_ends: tuple[float, ...] = ()  # those of `bounds` that only limit a curve's shape; not physical limits
+    shape_bounds: tuple[float, ...] = ()  # those of `bounds` that only limit the shape of a curve; not physical
     # Standard deviation of the values that models with different equations give for one car (`bench/strangers`).
     model_error: float = 0.0
     # Standard deviation of a prior about null, for an addition to the car of the vehicle file, such as a load. For such
@@ -73,13 +73,13 @@ class Parameter:
 
     @property
     def hard_bounds(self) -> tuple[float, ...]:
-        """Bounds at which an estimate is invalid: `physical_bounds`; none for a parameter with `family_ends`."""
-        return () if self.family_ends else self.physical_bounds
+        """Bounds at which an estimate is invalid: `physical_bounds`; none for a parameter with `shape_bounds`."""
+        return () if self.shape_bounds else self.physical_bounds
 
     @property
     def physical_bounds(self) -> tuple[float, ...]:
-        """Bounds that the interval of a named effect must not reach: all but null, theory and `family_ends`."""
-        return tuple(bound for bound in self.bounds if bound not in (self.null, self.theory, *self.family_ends))
+        """Bounds that the interval of a named effect must not reach: all but null, theory and `shape_bounds`."""
+        return tuple(bound for bound in self.bounds if bound not in (self.null, self.theory, *self.shape_bounds))
 
     def check(self, value: float, key: str) -> float:
         """The value as a float. Raises ConfigurationError, naming the key, if it is not a number within the bounds."""

@@ -17,7 +17,7 @@ PARAMETERS = (
               source="wet road 0.6-0.8, dry asphalt relative to a test drum 1.0-1.3; bounds for unknown tyres",
               model_error=0.1),
     Parameter("curvature", "1", null=1.0, initial=1.6, bounds=(0.05, 8.0), meaning="ratio of true 1 - E to the file's",
-              source="published passenger tyres: E -8 to 0.5, so 1 - E 0.5 to 9", family_ends=(0.05, 8.0)),
+              source="published passenger tyres: E -8 to 0.5, so 1 - E 0.5 to 9", shape_bounds=(0.05, 8.0)),
 )
 
 

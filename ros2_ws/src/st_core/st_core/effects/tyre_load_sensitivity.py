@@ -30,7 +30,7 @@ class TyreLoadSensitivity(Effect):
     parameter = Parameter("factor", "1", null=1.0, initial=1.8, bounds=(0.5, 5.0),
                           meaning="ratio of the load at maximum stiffness to the file's",
                           source="published passenger tyres: p_ky2 1.0 to 2.8; at 5, K is proportional to load within "
-                                 "5 %", family_ends=(5.0,))
+                                 "5 %", shape_bounds=(5.0,))
 
     @staticmethod
     def vehicle(vehicle, theta):
